@@ -40,6 +40,7 @@ _OPEN_STEPS = 10.0
 _ASIDE_ROW = alternatives(2).index(ASIDE)
 """Its place among `alternatives` of rigs of several cameras."""
 _FOCAL_ROW = alternatives(1).index(FOCAL)
+"""The same for any rig."""
 _HALVINGS = 24
 _FAR = 32.0
 """Bounds are no larger [m, deg]; they are found to micrometres."""
@@ -116,12 +117,14 @@ def _told(watch: WatchState, k: int, config: WatchConfig, is_small: bool) -> Tol
         return None
     # Cameras that look aside by a step show a slope between the near steps and no bend. Lenses that are a step off are
     # told by `suspicions`.
-    far_too = k == _ASIDE_ROW or is_small
+    is_small_focal = is_small and k == _FOCAL_ROW
+    far_too = k == _ASIDE_ROW or is_small_focal
     asked = num * (np.arange(len(num)) < (len(num) if far_too else 2))
     terms = np.sqrt(asked)[:, None] * np.stack([STEPS, -(STEPS**2)], axis=1)
     slope, bend = np.linalg.lstsq(terms, np.sqrt(asked) * gain, rcond=None)[0]
     moved = (0.5 * (moves[0] - moves[1]))[AS_LEVELS]
-    by_way = lens_way.told(watch.lens) if is_small and k == _FOCAL_ROW and bend >= _LEAST_BEND_NATS else None
+    # Masks that no lens bends at all are blurred: what solves with other lenses differ is then no distance either.
+    by_way = lens_way.told(watch.lens) if is_small_focal and bend >= _LEAST_BEND_NATS else None
     if by_way is not None:
         return Told(*by_way, moved)
     if bend < (_LEAST_BEND_OF_SMALL_NATS if is_small else _LEAST_BEND_NATS):
