@@ -97,7 +97,7 @@ def _lenses(names: tuple[str, ...]) -> list[int]:
     return [k for k, name in enumerate(names) if name != WIDTH]
 
 
-class Told(NamedTuple):
+class SizeTold(NamedTuple):
     """What the frames say of the size of one of `alternatives`, in steps, and how far the pose moves for each."""
 
     at: float
@@ -106,7 +106,7 @@ class Told(NamedTuple):
     """Left [m], ahead [m], heading [rad]."""
 
 
-def _told(watch: WatchState, k: int, config: WatchConfig, is_small: bool) -> Told | None:
+def _told(watch: WatchState, k: int, config: WatchConfig, is_small: bool) -> SizeTold | None:
     """A Gaussian about what a parabola through the costs says, wide open where they say nothing; None where nothing was
     asked.
 
@@ -126,11 +126,11 @@ def _told(watch: WatchState, k: int, config: WatchConfig, is_small: bool) -> Tol
     # Masks that no lens bends at all are blurred: what solves with other lenses differ is then no distance either.
     by_way = lens_way.told(watch.lens) if is_small_focal and bend >= _LEAST_BEND_NATS else None
     if by_way is not None:
-        return Told(*by_way, moved)
+        return SizeTold(*by_way, moved)
     if bend < (_LEAST_BEND_OF_SMALL_NATS if is_small else _LEAST_BEND_NATS):
-        return Told(0.0, _OPEN_STEPS**2, moved)
+        return SizeTold(0.0, _OPEN_STEPS**2, moved)
     variance = 0.5 / (bend * config.share * float(num[:2].mean()))
-    return Told(0.5 * slope / bend, variance, moved)
+    return SizeTold(0.5 * slope / bend, variance, moved)
 
 
 def _of_calibration(watch: WatchState, k: int, config: WatchConfig, is_small: bool = False) -> Rows:
@@ -139,7 +139,7 @@ def _of_calibration(watch: WatchState, k: int, config: WatchConfig, is_small: bo
     return _NOTHING if told is None else off_by_far(told, PROBABILITY)
 
 
-def off_by_far(told: Told, before: float) -> Rows:
+def off_by_far(told: SizeTold, before: float) -> Rows:
     """A calibration that is off by far more than they are, as probable as `before` until the drive says more."""
     exact, aside = told.variance + _EXACT_STEPS**2, told.variance + _WIDE_STEPS**2
     nats = 0.5 * (told.at**2 * (1.0 / exact - 1.0 / aside) - np.log(aside / exact))

@@ -14,7 +14,7 @@ from semloc_jax.cameras.other_lenses import FOCAL_SHARE
 from semloc_jax.evaluation.mixture_bounds import Causes
 from semloc_jax.localization.other_calibrations import FOCAL, alternatives
 from semloc_jax.localization.watch_sums import WatchState, means_of
-from semloc_jax.localization.weighed_faults import PROBABILITY, Told, as_causes, off_by_far
+from semloc_jax.localization.weighed_faults import PROBABILITY, SizeTold, as_causes, off_by_far
 
 _OWN_M = 0.015
 """How much higher or lower a vehicle stands by its load, one standard deviation. Ours. What the map leaves open of its
@@ -47,7 +47,7 @@ def with_height(
     height_m = float(watch.stance.total[0]) / num
     variance_m2 = float(watch.stance.left_open[0]) / num / max(num, 1.0) + _OWN_M**2
     # A lens that is stated too long puts the vehicle higher; the right one is shorter.
-    told = Told(-height_m / step_m, variance_m2 / step_m**2, (0.5 * (moves[0] - moves[1]))[AS_LEVELS])
+    told = SizeTold(-height_m / step_m, variance_m2 / step_m**2, (0.5 * (moves[0] - moves[1]))[AS_LEVELS])
     probability, mean, sigma = off_by_far(told, PROBABILITY)
     mounts_too = probability / (1.0 + probability)
     found = as_causes((mounts_too, mean, sigma), own_sigma, freedom)
