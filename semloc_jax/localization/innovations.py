@@ -52,6 +52,8 @@ class Innovations(NamedTuple):
     """Sums, signed, of forward, left and heading over their standard deviations."""
     side_variance: Float[np.ndarray, ""] = np.float64(0.0)
     """Of these sums where covariances are exact."""
+    last: Float[np.ndarray, "2"] = np.zeros(2)
+    """Difference along the way in the last frame [m], and its variance [m^2]."""
 
 
 def learned(
@@ -73,11 +75,20 @@ def learned(
     keep, longer = 1.0 - 1.0 / _MEMORY_FRAMES, 1.0 - 1.0 / _SIDE_FRAMES
     sums = zip(
         (keep, keep, keep, keep, longer, longer**2),
-        state,
+        state[:-1],
         (min(chi2, _MOST), squares, away**2, 1.0, to_side, 1.0),
         strict=True,
     )
-    return Innovations(*(np.asarray(share * old + new, np.float64) for share, old, new in sums))
+    last = np.array([difference[0], covariance[0, 0]], np.float64)
+    return Innovations(*(np.asarray(share * old + new, np.float64) for share, old, new in sums), last)
+
+
+def along(state: Innovations) -> tuple[float, float, float]:
+    """Of the last frames along the way: how many they are, mean squared difference of measured and predicted pose
+    [m^2], and the mean of the same over its variance."""
+    num = float(state.num)
+    asked = max(num, 1e-9)
+    return num, float(state.away[0]) / asked, float(state.squares[0]) / asked
 
 
 class Doubt(NamedTuple):

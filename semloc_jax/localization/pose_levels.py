@@ -27,6 +27,8 @@ from semloc_jax.localization.other_calibrations import alternatives
 from semloc_jax.localization.separation import STAY, Separation
 from semloc_jax.localization.track_config import TrackConfig
 from semloc_jax.localization.track_state import TrackerState
+from semloc_jax.localization.weighed_height import with_height
+from semloc_jax.localization.weighed_motion import with_motion
 
 _OF_LEVELS = [1, 0, 5]
 """Lateral, longitudinal, heading in a tangent."""
@@ -34,10 +36,13 @@ _LEAST_VARIANCE = 1e-12
 """Of a pose [m^2, rad^2]: none is surer."""
 _UNTOLD_DEG = float(np.degrees(0.5 / 600.0))
 """What no frame tells of the heading of sound cameras: masks that lie half a pixel aside, at 600 px a radian."""
-_NOT_EXCLUDED = "another lens or elements of the map that were moved are not excluded yet: more way tells"
 _ALONE = (
     "all that was in view is of one kind or on one side, and no drive tells whether it was moved as a whole: state how "
     "far the map may be off (--map-sigma-m)"
+)
+_NOT_EXCLUDED = (
+    "another lens, elements of the map that were moved or an error of wheels and clocks are not excluded yet: more way "
+    "tells"
 )
 
 
@@ -163,6 +168,10 @@ def known_of(
     is_small = rig.finer > 1
     is_stated = map_sigma[0] > 0.0
     weighed = weighed_faults.weighed(state.watch, names, sigma, freedom, config.watch, is_small, is_stated)
+    if is_small:
+        camera_m = float(np.asarray(rig.T_base_cam, np.float64)[:, 2, 3].mean())
+        weighed = with_height(weighed, state.watch, camera_m, sigma, freedom)
+    weighed = with_motion(weighed, state.innovations, sigma, freedom)
     still = weighed_faults.reach(weighed, config.health.integrity.risk / 6.0)
     sound = weighed_faults.of_sound_ones(state.watch, names, config.watch, is_small)
     remembered = (way, aside_rad)

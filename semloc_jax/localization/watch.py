@@ -12,15 +12,16 @@ from jaxtyping import Float
 from semloc_jax.cameras import Rig
 from semloc_jax.fusion.measurements import FusedPose
 from semloc_jax.geometry import rigid
-from semloc_jax.localization import lens_sign, stance_sums
+from semloc_jax.localization import lens_sign, lens_way, stance_sums
 from semloc_jax.localization.course import course_of, remembered_rad
 from semloc_jax.localization.following import FrameReport
 from semloc_jax.localization.frame_alignment import AlignmentConfig
 from semloc_jax.localization.frame_in_map import FrameInMap
+from semloc_jax.localization.lens_way import LensWay
 from semloc_jax.localization.moved_elements import moves
-from semloc_jax.localization.other_calibrations import OTHER_SIGN, STEPS, alternatives, changed_rigs, widths
+from semloc_jax.localization.other_calibrations import FOCAL, OTHER_SIGN, STEPS, alternatives, changed_rigs, widths
 from semloc_jax.localization.watch_config import WatchConfig
-from semloc_jax.localization.watch_sums import Tried, WatchState, asked_now, far_side, learned
+from semloc_jax.localization.watch_sums import Tried, WatchState, asked_now, far_sides, learned
 from semloc_jax.runtime.memory import once_for_each
 
 _Again = Callable[[tuple[Rig, ...], Sequence[float], Sequence[int], int], tuple[np.ndarray, np.ndarray]]
@@ -67,22 +68,26 @@ def looked(
     own = cache(lambda: float(solved(_ALONE(rig), [0.0], [0])[0][0]))
     again = partial(_again, solved=solved, own=own, T=T, score=view.found.score, config=config)
     every = alternatives(len(rig.names))
-    names = asked_now(watch, every, config)
-    sides = [far_side(watch, every, name) for name in names]
+    is_small = rig.finer > 1
+    names = asked_now(watch, every, config, is_small)
+    sides = [far_sides(watch, every, name, is_small) for name in names]
     tried = [_tried(*one, rig, again, config) for one in zip(names, sides, strict=True)]
     for _, other in tried:
         if other is not None:
             watch = watch._replace(sign=lens_sign.learned(watch.sign, *other))
+    for steps, _ in tried if is_small else ():
+        if steps.name == FOCAL:
+            watch = watch._replace(lens=_by_way(watch.lens, steps, view, fused))
     watch = _leaned(watch, fused.T_map_base, T, frame, way_m)
     return learned(watch, every, aside, [steps for steps, _ in tried], profiles, config)
 
 
 def _tried(
-    name: str, side: int | None, rig: Rig, again: _Again, config: WatchConfig
+    name: str, sides: tuple[int, ...], rig: Rig, again: _Again, config: WatchConfig
 ) -> tuple[Tried, tuple[float, np.ndarray] | None]:
-    """The frame solved `again` with one thing of calibration or map changed, farther on one side where it is given; and
+    """The frame solved `again` with one thing of calibration or map changed, farther on the sides that are given; and
     what it says of the other sign of distortion, where that is asked, too."""
-    rigs, asked = changed_rigs(rig, name, config), [0, 1] if side is None else [0, 1, side + 2]
+    rigs, asked = changed_rigs(rig, name, config), [0, 1, *(side + 2 for side in sides)]
     with_other = len(rigs) > OTHER_SIGN
     found = again(rigs, widths(name, config), [*asked, OTHER_SIGN] if with_other else asked, len(asked))
     gain, moved = np.full(len(STEPS), np.nan), np.zeros((len(STEPS), 3))
@@ -118,6 +123,14 @@ def _again(
             # A frame that has not found its own best place yet gains by any second solve.
             gain[part] -= max(score - own(), 0.0)
     return gain, np.array([rigid.log(rigid.inverse(T) @ other)[_PLANE] for other in Ts])
+
+
+def _by_way(way: LensWay, steps: Tried, view: FrameReport, fused: FusedPose) -> LensWay:
+    """What the way says of the focal lengths after a look."""
+    variance = float(view.covariance[0, 0])
+    ahead_m = np.where(np.isfinite(steps.gain_nats), steps.moved[:, 0], np.nan)
+    gain = float(fused.covariance[0, 0]) / variance
+    return lens_way.learned(way, ahead_m, float(view.difference[0]), float(np.sqrt(variance)), gain)
 
 
 def _leaned(

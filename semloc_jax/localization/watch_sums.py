@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from semloc_jax.localization.lens_sign import SignState
+from semloc_jax.localization.lens_way import LensWay
 from semloc_jax.localization.other_calibrations import ASIDE, FOCAL, RADIAL, STEPS, WIDTH
 from semloc_jax.localization.stance_sums import StanceState
 from semloc_jax.localization.watch_config import WatchConfig
@@ -52,6 +53,8 @@ class WatchState(NamedTuple):
     """How the vehicle stood on the road."""
     sign: SignState = SignState()
     """What was said of lenses with the other sign of distortion."""
+    lens: LensWay = LensWay()
+    """What the way said of the focal lengths, where masks are small."""
 
 
 class Suspicion(NamedTuple):
@@ -65,12 +68,15 @@ class Suspicion(NamedTuple):
     """How far the pose would be off: forward [m], left [m], heading [rad]."""
 
 
-def asked_now(watch: WatchState, names: tuple[str, ...], config: WatchConfig) -> tuple[str, ...]:
+def asked_now(
+    watch: WatchState, names: tuple[str, ...], config: WatchConfig, is_small: bool = False
+) -> tuple[str, ...]:
     """Which of the `alternatives` the next frame is asked for: all but turns of single cameras at the start of a drive,
-    later one after another."""
+    later one after another. Small masks are asked for the focal lengths every time: it takes a way to tell them."""
     if int(watch.num_frames) < config.eager_looks:
         return tuple(name for name in names if name in (FOCAL, RADIAL, WIDTH, ASIDE))
-    return (names[int(watch.num_frames) % len(names)],)
+    turn = names[int(watch.num_frames) % len(names)]
+    return (FOCAL, turn) if is_small and turn != FOCAL else (turn,)
 
 
 def far_side(watch: WatchState, names: tuple[str, ...], name: str) -> int | None:
@@ -85,6 +91,17 @@ def far_side(watch: WatchState, names: tuple[str, ...], name: str) -> int | None
     mean = watch.gain[k : k + 2] / watch.num[k : k + 2]
     side = int(np.argmax(mean))
     return side if mean[side] > 0.0 else None
+
+
+def far_sides(watch: WatchState, names: tuple[str, ...], name: str, is_small: bool) -> tuple[int, ...]:
+    """The sides (0 up, 1 down) on which a frame is asked for a far change of an alternative, too.
+
+    Small masks are asked for focal lengths on both: what a near one moves is less than what their pixels leave open.
+    """
+    if is_small and name == FOCAL:
+        return (0, 1)
+    side = far_side(watch, names, name)
+    return () if side is None else (side,)
 
 
 def learned(
@@ -105,10 +122,10 @@ def learned(
         profiles: Costs of every one of `GROUPS` at `moves`.
         config: Memory.
     """
-    size = len(STEPS) * len(names)
+    size, beside = len(STEPS) * len(names), {"stance": watch.stance, "sign": watch.sign, "lens": watch.lens}
     if watch.num.shape != (size,):
         zeros = (np.zeros(size), np.zeros(size), np.zeros(3 * size), np.zeros(profiles.size))
-        watch = WatchState(*zeros, num_frames=watch.num_frames, stance=watch.stance, sign=watch.sign)
+        watch = WatchState(*zeros, num_frames=watch.num_frames)._replace(**beside)
     keep = np.exp(-1.0 / config.memory_frames)
     kept = np.exp(-1.0 / max(config.memory_frames, config.memory_looks * len(names)))
     new, gain, moved = np.zeros(size), np.zeros(size), np.zeros((size, 3))
@@ -126,8 +143,7 @@ def learned(
         num_looks=np.float64(keep * watch.num_looks + usable),
         num_frames=np.int64(watch.num_frames + 1),
         way_m=np.float64(0.0),
-        stance=watch.stance,
-        sign=watch.sign,
+        **beside,
     )
 
 

@@ -15,14 +15,15 @@ from scipy.special import expit, logit, stdtr
 
 from semloc_jax.alignment.frame_levels import AS_LEVELS
 from semloc_jax.evaluation.mixture_bounds import Causes
+from semloc_jax.localization import lens_way
 from semloc_jax.localization.integrity import LEVEL_UNITS
 from semloc_jax.localization.moved_elements import CLASSES, near, profile_of
-from semloc_jax.localization.other_calibrations import ASIDE, STEPS, WIDTH, alternatives
+from semloc_jax.localization.other_calibrations import ASIDE, FOCAL, STEPS, WIDTH, alternatives
 from semloc_jax.localization.watch import HEADING_HELD_RAD
 from semloc_jax.localization.watch_config import WatchConfig
 from semloc_jax.localization.watch_sums import WatchState, means_of
 
-_PROBABILITY = 0.005
+PROBABILITY = 0.005
 """Of each fault before the drive: one in two hundred. Ours."""
 _WIDE_STEPS = 1.0
 """How far such a lens is off, one standard deviation, in the steps of the watch. Ours."""
@@ -32,12 +33,15 @@ _LEAST_BEND_NATS = 0.05
 """What a step off must cost a frame at least for a frame to tell. Country roads with lines, dashes and posts alone have
 0.1 to 0.6, streets 1 to 5: with less a lens may be anything that lenses are before the drive."""
 _LEAST_BEND_OF_SMALL_NATS = 0.8
-"""The same of small masks (`perception.finer_masks`): there what they like is told by their pixels. A real drive of
-400 x 120 px with exact masks likes a lens that is 2.5 % longer by 0.4 to 0.8 nats a frame."""
+"""The same of small masks (`perception.finer_masks`): there what they like is told by their pixels and by how much of
+the map is in view. A real drive of 400 x 120 px with exact masks likes a lens that is 2.5 to 5 % longer by 0.6 nats a
+frame; the same masks held against contours that are chosen once for all lenses like one that is 4 % shorter by 1."""
 _OPEN_STEPS = 10.0
 """Standard deviation of a size that frames do not tell. Ours."""
 _ASIDE_ROW = alternatives(2).index(ASIDE)
 """Its place among `alternatives` of rigs of several cameras."""
+_FOCAL_ROW = alternatives(1).index(FOCAL)
+"""The same for any rig."""
 _HALVINGS = 24
 _FAR = 32.0
 """Bounds are no larger [m, deg]; they are found to micrometres."""
@@ -47,9 +51,9 @@ _MOST_NATS = 50.0
 """More is certainty."""
 
 
-_Rows = tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]
+Rows = tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]
 """Probability, mean and sigma of places: left [m], ahead [m], heading [rad]."""
-_NOTHING: _Rows = np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3))
+_NOTHING: Rows = np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3))
 
 
 def weighed(
@@ -76,7 +80,12 @@ def weighed(
     if len(watch.num):
         rows += [_of_calibration(watch, k, config, is_small) for k in _lenses(names)]
         rows += [_of_class(watch, name, config, is_stated) for name in CLASSES]
-    probability, mean, sigma = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+    return as_causes(tuple(np.concatenate(parts) for parts in zip(*rows, strict=True)), own_sigma, freedom)
+
+
+def as_causes(rows: Rows, own_sigma: Float[np.ndarray, "3"], freedom: Float[np.ndarray, "3"]) -> Causes:
+    """The same places with what the pose without faults is unsure of; further arguments as `weighed`."""
+    probability, mean, sigma = rows
     total = np.hypot(sigma * LEVEL_UNITS, own_sigma)
     # What costs leave open has the tails of a Gaussian (Welch and Satterthwaite).
     return Causes(probability, mean * LEVEL_UNITS, total, freedom * (total / own_sigma) ** 4)
@@ -91,7 +100,7 @@ def _lenses(names: tuple[str, ...]) -> list[int]:
     return [k for k, name in enumerate(names) if name != WIDTH]
 
 
-class _Told(NamedTuple):
+class SizeTold(NamedTuple):
     """What the frames say of the size of one of `alternatives`, in steps, and how far the pose moves for each."""
 
     at: float
@@ -100,9 +109,9 @@ class _Told(NamedTuple):
     """Left [m], ahead [m], heading [rad]."""
 
 
-def _told(watch: WatchState, k: int, config: WatchConfig, is_small: bool) -> _Told | None:
+def _told(watch: WatchState, k: int, config: WatchConfig, is_small: bool) -> SizeTold | None:
     """A Gaussian about what a parabola through the costs says, wide open where they say nothing; None where nothing was
-    asked, or where small masks say little.
+    asked.
 
     A frame says so much of a size as its costs bend; of the frames, `WatchConfig.share` is new.
     """
@@ -111,26 +120,33 @@ def _told(watch: WatchState, k: int, config: WatchConfig, is_small: bool) -> _To
         return None
     # Cameras that look aside by a step show a slope between the near steps and no bend. Lenses that are a step off are
     # told by `suspicions`.
-    asked = num * (np.arange(len(num)) < (len(num) if k == _ASIDE_ROW else 2))
+    is_small_focal = is_small and k == _FOCAL_ROW
+    far_too = k == _ASIDE_ROW or is_small_focal
+    asked = num * (np.arange(len(num)) < (len(num) if far_too else 2))
     terms = np.sqrt(asked)[:, None] * np.stack([STEPS, -(STEPS**2)], axis=1)
     slope, bend = np.linalg.lstsq(terms, np.sqrt(asked) * gain, rcond=None)[0]
     moved = (0.5 * (moves[0] - moves[1]))[AS_LEVELS]
-    if bend < _LEAST_BEND_NATS:
-        return _Told(0.0, _OPEN_STEPS**2, moved)
-    if is_small and bend < _LEAST_BEND_OF_SMALL_NATS:
-        return None
+    # Masks that no lens bends at all are blurred: what solves with other lenses differ is then no distance either.
+    by_way = lens_way.told(watch.lens) if is_small_focal and bend >= _LEAST_BEND_NATS else None
+    if by_way is not None:
+        return SizeTold(*by_way, moved)
+    if bend < (_LEAST_BEND_OF_SMALL_NATS if is_small else _LEAST_BEND_NATS):
+        return SizeTold(0.0, _OPEN_STEPS**2, moved)
     variance = 0.5 / (bend * config.share * float(num[:2].mean()))
-    return _Told(0.5 * slope / bend, variance, moved)
+    return SizeTold(0.5 * slope / bend, variance, moved)
 
 
-def _of_calibration(watch: WatchState, k: int, config: WatchConfig, is_small: bool = False) -> _Rows:
+def _of_calibration(watch: WatchState, k: int, config: WatchConfig, is_small: bool = False) -> Rows:
     """One of `alternatives` that is off by far more than calibrations are."""
     told = _told(watch, k, config, is_small)
-    if told is None:
-        return _NOTHING
+    return _NOTHING if told is None else off_by_far(told, PROBABILITY)
+
+
+def off_by_far(told: SizeTold, before: float) -> Rows:
+    """A calibration that is off by far more than they are, as probable as `before` until the drive says more."""
     exact, aside = told.variance + _EXACT_STEPS**2, told.variance + _WIDE_STEPS**2
     nats = 0.5 * (told.at**2 * (1.0 / exact - 1.0 / aside) - np.log(aside / exact))
-    probability = float(expit(logit(_PROBABILITY) + nats))
+    probability = float(expit(logit(before) + nats))
     kept = _WIDE_STEPS**2 / aside
     size, spread = told.at * kept, np.sqrt(told.variance * kept)
     return np.array([probability]), (size * told.moved)[None], np.abs(spread * told.moved)[None]
@@ -139,9 +155,9 @@ def _of_calibration(watch: WatchState, k: int, config: WatchConfig, is_small: bo
 def aside(watch: WatchState, names: tuple[str, ...], config: WatchConfig) -> float:
     """Probability that all cameras look aside alike, by the masks; arguments as `weighed`."""
     if ASIDE not in names or not len(watch.num):
-        return _PROBABILITY
+        return PROBABILITY
     told, _, _ = _of_calibration(watch, _ASIDE_ROW, config)
-    return float(told[0]) if len(told) else _PROBABILITY
+    return float(told[0]) if len(told) else PROBABILITY
 
 
 def heading_if_aside(watch: WatchState, names: tuple[str, ...], config: WatchConfig) -> tuple[float, float] | None:
@@ -172,7 +188,7 @@ def of_sound_ones(
     return variance * LEVEL_UNITS**2
 
 
-def _of_class(watch: WatchState, name: str, config: WatchConfig, is_stated: bool) -> _Rows:
+def _of_class(watch: WatchState, name: str, config: WatchConfig, is_stated: bool) -> Rows:
     """Elements of one kind that were moved: any of the places where they are looked at may be theirs.
 
     The pose that was found is that of all others; if it is these that are right, it is where they fit. Where nothing of
@@ -186,7 +202,7 @@ def _of_class(watch: WatchState, name: str, config: WatchConfig, is_stated: bool
     nats = -config.share * costs
     here = float(np.max(nats[near(places)]))
     tells = -np.expm1(-np.ptp(nats)) if is_stated else 1.0
-    odds = tells * _PROBABILITY / (1.0 - _PROBABILITY) * np.exp(np.minimum(nats - here, _MOST_NATS)) / len(places)
+    odds = tells * PROBABILITY / (1.0 - PROBABILITY) * np.exp(np.minimum(nats - here, _MOST_NATS)) / len(places)
     mean = np.zeros((len(places), 3))
     mean[:, int(name.endswith("ahead"))] = places
     return odds / (1.0 + odds.sum()), mean, np.zeros_like(mean)

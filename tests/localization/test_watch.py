@@ -15,7 +15,7 @@ from semloc_jax.localization.stance_sums import StanceState, mount_tilt_rad
 from semloc_jax.localization.stance_sums import learned as stood
 from semloc_jax.localization.suspicions import suspicions
 from semloc_jax.localization.watch_config import WatchConfig
-from semloc_jax.localization.watch_sums import Tried, WatchState, asked_now, far_side, learned
+from semloc_jax.localization.watch_sums import Tried, WatchState, asked_now, far_side, far_sides, learned
 
 CONFIG = WatchConfig()
 LEVELS = ProtectionLevels(0.05, 0.1, 0.12)
@@ -165,6 +165,14 @@ def test_the_other_calibrations_take_turns():
     at = [asked_now(WatchState(num_frames=np.int64(k)), alternatives(2), CONFIG) for k in range(CONFIG.eager_looks + 8)]
     assert set(at[: CONFIG.eager_looks]) == {("focal", "radial", "width", "yaw all")}
     assert sorted(name for (name,) in at[CONFIG.eager_looks :]) == sorted(alternatives(2))
+
+
+def test_small_masks_are_asked_for_the_focal_lengths_in_every_look_and_on_both_sides():
+    at = [asked_now(WatchState(num_frames=np.int64(k)), alternatives(1), CONFIG, True) for k in range(24)]
+    assert all("focal" in names for names in at)
+    assert [names for names in at[CONFIG.eager_looks :]].count(("focal",)) == 4
+    sides = [far_sides(WatchState(), alternatives(1), name, is_small=True) for name in ("focal", "radial")]
+    assert sides == [(0, 1), ()]
 
 
 def test_four_cameras_do_not_forget_what_the_start_of_a_drive_told():

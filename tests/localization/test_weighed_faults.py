@@ -5,11 +5,16 @@ import pytest
 
 from semloc_jax.alignment.class_profiles import GROUPS
 from semloc_jax.evaluation.mixture_bounds import RISK
-from semloc_jax.localization import separation, weighed_faults
+from semloc_jax.localization import innovations, separation, weighed_faults
+from semloc_jax.localization.innovations import Innovations
+from semloc_jax.localization.lens_way import LensWay
 from semloc_jax.localization.moved_elements import moves
 from semloc_jax.localization.other_calibrations import ASIDE, STEPS, alternatives
+from semloc_jax.localization.stance_sums import learned as stood
 from semloc_jax.localization.watch_config import WatchConfig
 from semloc_jax.localization.watch_sums import Tried, WatchState, learned
+from semloc_jax.localization.weighed_height import with_height
+from semloc_jax.localization.weighed_motion import with_motion
 
 CONFIG = WatchConfig()
 SHARE = RISK / 6.0
@@ -72,13 +77,36 @@ def test_the_place_that_a_wrong_lens_leaves_is_on_its_side():
     assert weighed_faults.reach(there, SHARE)[1, 1] == pytest.approx(0.0, abs=1e-4)
 
 
-def test_masks_too_coarse_for_a_lens_say_nothing_of_it():
-    """A real drive of 400 x 120 px likes a lens that is 2.5 % longer by 0.8 nats a frame; its lens is exact."""
+def small(state: WatchState) -> float:
+    """How far ahead or behind the right pose may be where masks are small [m]."""
+    causes = weighed_faults.weighed(state, alternatives(1), OWN, np.full(3, 20.0), CONFIG, is_small=True)
+    return float(np.abs(weighed_faults.reach(causes, SHARE)[:, 1]).max())
+
+
+@pytest.mark.parametrize(("at_steps", "is_held"), [(-0.1, True), (-0.8, False), (-1.6, False)])
+def test_what_small_masks_like_of_a_lens_is_told_by_the_way(at_steps, is_held):
+    """A real drive of 400 x 120 px likes a lens that is 2.5 % longer by 0.8 nats a frame, whose lens is exact: its
+    pixels. Its way says -0.1 +- 0.35 steps; with the focal length stated 2 and 5 % too long -0.9 and -1.3."""
     state = after(20, (0.8, -1.6))
-    small = weighed_faults.weighed(state, alternatives(1), OWN, np.full(3, 20.0), CONFIG, is_small=True)
-    assert np.max([-1.0, 1.0] @ weighed_faults.reach(small, SHARE)) < 0.1
-    # In usual images pixels are no reason: the lens is in doubt.
-    assert most(state)[1] > ALERT_M
+    assert small(state) > ALERT_M
+    one = np.float64(1.0)
+    way = LensWay(num=np.float64(40.0), squares=8.0 * one, products=-8.0 * at_steps * one, differences=40.0 * one)
+    assert (small(state._replace(lens=way)) < ALERT_M) == is_held
+
+
+@pytest.mark.parametrize(("height_m", "least_m", "most_m"), [(0.003, 0.0, ALERT_M), (0.086, 0.5, 1.2)])
+def test_a_horizontal_focal_length_that_is_off_shows_in_the_height_of_the_vehicle(height_m, least_m, most_m):
+    """Sound vehicles of country roads stand 0.3 cm high, a real one 1.0 cm, and 8.6 cm with the horizontal focal length
+    stated 5 % too long: 0.66 m behind, and no fit of a frame told it."""
+    state = after(8, (-5.0, -5.0))
+    stance = state.stance
+    for _ in range(10):
+        stance = stood(stance, np.array([height_m, 0.0, 0.0]), np.array([0.026, 0.0, 0.0]), 10.0)
+    state = state._replace(stance=stance)
+    freedom = np.full(3, 20.0)
+    causes = weighed_faults.weighed(state, alternatives(1), OWN, freedom, CONFIG)
+    reach_m = weighed_faults.reach(with_height(causes, state, 1.65, OWN, freedom), SHARE)[1, 1]
+    assert least_m < reach_m < most_m
 
 
 @pytest.mark.parametrize("gains", [(-0.1, -0.2), (0.0, 0.0), (0.3, -0.1)])
@@ -90,8 +118,7 @@ def test_frames_that_do_not_tell_the_lens_leave_it_what_it_is_before_the_drive(g
 
 def test_small_masks_whose_costs_do_not_bend_leave_the_lens_open_too():
     state = after(12, (0.3, -0.1))
-    small = weighed_faults.weighed(state, alternatives(1), OWN, np.full(3, 20.0), CONFIG, is_small=True)
-    assert np.max([-1.0, 1.0] @ weighed_faults.reach(small, SHARE)) > 0.2
+    assert small(state) > 0.2
 
 
 def test_lines_that_fit_ahead_of_posts_count_before_they_are_sure():
@@ -112,6 +139,24 @@ def test_posts_that_have_begun_to_tell_hold_the_level_open_until_they_have_told(
     begun, told = after(1, (-5.0, -5.0), rest=0.1), after(12, (-5.0, -5.0), rest=0.1)
     assert (most(begun, is_stated=True)[:2] > (1.2, 3.0)).all()
     assert (most(told, is_stated=True)[:2] < ALERT_M).all()
+
+
+@pytest.mark.parametrize(("differ_m", "least_m", "most_m"), [(0.05, 0.0, 0.2), (0.16, ALERT_M, 0.5)])
+def test_masks_and_motion_that_differ_leave_the_pose_as_open_whatever_masks_are_said_to_scatter(
+    differ_m, least_m, most_m
+):
+    """Frames of 400 x 120 px with an odometer that sticks: each differs from the motion by one of its sigmas (0.16 m),
+    no test of their sums speaks, and the pose is 0.25 m behind. On the sound drive it is 0.05 m."""
+    fits = Innovations()
+    for k in range(8):
+        difference = np.array([(-1.0) ** (k // 2) * differ_m, 0.0, 0.0, 0.0, 0.0, 0.0])
+        fits = innovations.learned(fits, 1.0, difference, np.diag([0.16, 0.1, 0.1, 0.01, 0.01, 0.01]) ** 2)
+    assert innovations.doubts(fits) == ()
+    state = after(8, (-5.0, -5.0))
+    freedom = np.full(3, 20.0)
+    causes = weighed_faults.weighed(state, alternatives(1), OWN, freedom, CONFIG)
+    reach_m = np.abs(weighed_faults.reach(with_motion(causes, fits, OWN, freedom), SHARE)[:, 1]).max()
+    assert least_m < reach_m < most_m
 
 
 def test_a_pose_between_two_explanations_is_off_by_the_way_to_one_of_them():
