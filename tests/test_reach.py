@@ -10,7 +10,7 @@ import pytest
 import semloc_jax
 from semloc_jax.bench.peer import PEERS
 from semloc_jax.cli.main import TEACHING, VERBS
-from tests.test_architecture import _all_imports, _files, _module_name
+from tests.test_architecture import PACKAGE, _all_imports, _files, _module_name
 
 WAITING: dict[str, str] = {}
 """Modules that nobody uses yet, with their reason."""
@@ -120,8 +120,17 @@ def _at_import() -> defaultdict[str, set[str]]:
 
 @pytest.mark.parametrize(("module", "most"), [("semloc_jax.reports.track", 400), ("semloc_jax.reports.frames", 240)])
 def test_a_run_loads_nothing_that_only_others_need(module, most):
-    """424 modules that a tracker loaded, 53 of them a simulation, cost each start a third of a second."""
+    """A tracker loaded 424 modules of ours, 53 of them a simulation that only a run with faults needs."""
     loaded = loaded_with(module)
     heavy = {"semloc_jax.simulation", "semloc_jax.learning", "semloc_jax.explorer", "semloc_jax.mapping"}
     assert not loaded & {*heavy, "optimistix", "lineax", "scipy.optimize", "scipy.ndimage", "scipy.fft"}
     assert 100 < len(loaded) < most
+
+
+@pytest.mark.parametrize("verb", ["track", "localize"])
+def test_a_verb_asks_for_a_simulation_only_where_a_fault_is_wanted(verb):
+    """What `run` itself imports it loads in every run."""
+    tree = ast.parse((PACKAGE / "cli" / f"{verb}.py").read_text(encoding="utf-8"))
+    run = next(node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == "run")
+    named = {node.module for node in ast.walk(run) if isinstance(node, ast.ImportFrom)}
+    assert named and not any(loaded_with(name) & {"semloc_jax.simulation"} for name in named)
