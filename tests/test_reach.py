@@ -123,7 +123,7 @@ def test_a_run_loads_nothing_that_only_others_need(module, most):
     """A tracker loaded 424 modules of ours, 53 of them a simulation that only a run with faults needs."""
     loaded = loaded_with(module)
     heavy = {"semloc_jax.simulation", "semloc_jax.learning", "semloc_jax.explorer", "semloc_jax.mapping"}
-    assert not loaded & {*heavy, "optimistix", "lineax", "scipy.optimize", "scipy.ndimage", "scipy.fft"}
+    assert not loaded & {*heavy, "optimistix", "lineax", "scipy.optimize", "scipy.ndimage"}
     assert 100 < len(loaded) < most
 
 

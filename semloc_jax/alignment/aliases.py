@@ -8,9 +8,7 @@ explains the masks nearly as well, and a search that never looked there cannot k
 from dataclasses import dataclass
 
 import numpy as np
-
-from semloc_jax import native
-from semloc_jax.native.plan_overlap import overlap_along_axes
+from scipy.fft import irfft2, next_fast_len, rfft2
 
 
 @dataclass(frozen=True)
@@ -57,8 +55,14 @@ def alias_shifts(
         return np.zeros((0, 2))
     road = road_direction(tangents_xy, length_m, T_local_base[:2, 0])
     frame = np.array([[road[0], road[1]], [-road[1], road[0]]])
-    drawn = _drawn(points_xy @ frame.T, tangents_xy @ frame.T, channel, length_m, config.cell_m)
-    own, beside = _profiles(*_overlap(*drawn, config))
+    overlap = _overlap(*_drawn(points_xy @ frame.T, tangents_xy @ frame.T, channel, length_m, config.cell_m), config)
+    num = round(config.along_m / config.cell_m), round(config.across_m / config.cell_m)
+    # A band of half a metre: lines are not quite straight.
+    band = round(0.5 / config.cell_m)
+    along = overlap[:, num[1] - band : num[1] + band + 1].max(axis=1)
+    across = overlap[num[0] - band : num[0] + band + 1].max(axis=0)
+    whole = max(float(overlap[num[0], num[1]]), 1e-9)
+    own, beside = along / whole, across / whole
     shifts = [(s, 0.0) for s in _peaks(own, config, config.least_along_m, config.num_along)]
     shifts += [(0.0, s) for s in _peaks(beside, config, config.least_across_m, config.num_across)]
     known = [(s, 0.0) for s in _shortest(own, config, config.least_along_m)]
@@ -88,32 +92,10 @@ def _drawn(
     return drawn.reshape(-1, 2), np.repeat(channel, num), np.repeat(length_m / num, num)
 
 
-def _profiles(along: np.ndarray, across: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Share of the contour that falls on contour at each shift along and across the road."""
-    whole = max(float(along[len(along) // 2, along.shape[1] // 2]), 1e-9)
-    return along.max(axis=0) / whole, across.max(axis=0) / whole
-
-
-def _overlap(
-    points: np.ndarray, channel: np.ndarray, length_m: np.ndarray, config: AliasConfig
-) -> tuple[np.ndarray, np.ndarray]:
-    """How much contour falls on contour of its class at each shift along the road and in a band across it, and at each
-    shift across the road and in a band along it, float[band shift] each."""
+def _overlap(points: np.ndarray, channel: np.ndarray, length_m: np.ndarray, config: AliasConfig) -> np.ndarray:
+    """How much contour falls on contour of its class at each shift, float[2a+1 2b+1], by FFT of the plan view."""
     cell = np.floor((points - points.min(axis=0)) / config.cell_m).astype(int)
     reach = round(config.along_m / config.cell_m), round(config.across_m / config.cell_m)
-    # A band of half a metre: lines are not quite straight.
-    band = round(0.5 / config.cell_m)
-    if native.is_available():
-        return overlap_along_axes(cell, channel, length_m, reach, band)
-    whole = _overlap_by_fft(cell, channel, length_m, reach)
-    along, across = (slice(most - band, most + band + 1) for most in reach)
-    return whole[:, across].T, whole[along]
-
-
-def _overlap_by_fft(cell: np.ndarray, channel: np.ndarray, length_m: np.ndarray, reach: tuple[int, int]) -> np.ndarray:
-    """How much contour falls on contour of its class at each shift of up to `reach` cells, float[2a+1 2b+1]."""
-    from scipy.fft import irfft2, next_fast_len, rfft2
-
     size = tuple(next_fast_len(int(cell[:, axis].max()) + 1 + reach[axis], True) for axis in (0, 1))
     power: np.ndarray | float = 0.0
     for own in np.unique(channel):

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from semloc_jax import native
-from semloc_jax.alignment.aliases import AliasConfig, _overlap, _overlap_by_fft, alias_shifts, road_direction
+from semloc_jax.alignment.aliases import AliasConfig, alias_shifts, road_direction
 from semloc_jax.alignment.candidates import planar
 
 
@@ -94,16 +93,3 @@ def test_no_map_has_no_aliases():
 def test_the_road_runs_to_the_side_that_the_vehicle_looks_to():
     tangents = np.array([[1.0, 0.0], [-1.0, 0.0], [0.99, 0.1]])
     assert road_direction(tangents, np.ones(3), np.array([-1.0, 0.0]))[0] < -0.99
-
-
-@pytest.mark.skipif(not native.is_available(), reason="no kernels")
-def test_kernel_and_fourier_transform_find_the_same_overlap():
-    """Three classes of random points: length on length at each of 2 x 5 x 161 and 2 x 5 x 65 shifts."""
-    random = np.random.default_rng(4)
-    points, channel = random.uniform(0.0, 40.0, (3000, 2)), random.integers(0, 3, 3000)
-    length_m, config = random.uniform(0.1, 0.5, 3000), AliasConfig(along_m=20.0)
-    cell = np.floor((points - points.min(axis=0)) / config.cell_m).astype(int)
-    whole = _overlap_by_fft(cell, channel, length_m, (80, 32))
-    along, across = _overlap(points, channel, length_m, config)
-    np.testing.assert_allclose(along, whole[:, 30:35].T, atol=1e-4 * whole.max())
-    np.testing.assert_allclose(across, whole[78:83], atol=1e-4 * whole.max())

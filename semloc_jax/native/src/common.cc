@@ -1,7 +1,6 @@
 // XLA custom calls that know no camera, and masks. Every operand may be batched by jax.vmap; see
 // semloc_jax/residuals/native_kernels.py for them.
 #include "operands.h"
-#include "overlap.h"
 #include "ramps.h"
 
 namespace semloc {
@@ -101,28 +100,5 @@ extern "C" void semloc_pack_bytes(int32_t num_levels, const uint8_t* const* byte
     semloc::interleave(bytes[level], width[level], end, texels);
     std::fill(texels + end, texels + count[level], 0u);
     texels += count[level];
-  }
-}
-
-// How much length of points falls on length of points of the same class at shifts along an axis of up to its reach, and
-// across it of up to `band` cells: for both axes sums [2 band + 1, 2 reach + 1], added to. Points lie in cells [n 2], class
-// after class, which begin at `starts`, the last of which is n.
-extern "C" void semloc_overlap(int32_t num_classes, const int32_t* starts, const int32_t* cell, const float* length,
-                               const int32_t* size, const int32_t* reach, int32_t band, float* along, float* across) {
-  thread_local std::vector<float> zeros[2];
-  semloc::PlanRows first(size[0], size[1], reach[0], band, zeros[0]), second(size[1], size[0], reach[1], band, zeros[1]);
-  for (int32_t k = 0; k < num_classes; ++k) {
-    for (int32_t n = starts[k]; n < starts[k + 1]; ++n) {
-      first.add(cell[2 * n], cell[2 * n + 1], length[n]);
-      second.add(cell[2 * n + 1], cell[2 * n], length[n]);
-    }
-    for (int32_t n = starts[k]; n < starts[k + 1]; ++n) {
-      first.add_shifted(cell[2 * n], cell[2 * n + 1], length[n], along);
-      second.add_shifted(cell[2 * n + 1], cell[2 * n], length[n], across);
-    }
-    for (int32_t n = starts[k]; n < starts[k + 1]; ++n) {
-      first.clear(cell[2 * n], cell[2 * n + 1]);
-      second.clear(cell[2 * n + 1], cell[2 * n]);
-    }
   }
 }
