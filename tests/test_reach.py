@@ -2,12 +2,15 @@
 
 import ast
 import re
+from collections import defaultdict
 from functools import cache
+
+import pytest
 
 import semloc_jax
 from semloc_jax.bench.peer import PEERS
 from semloc_jax.cli.main import TEACHING, VERBS
-from tests.test_architecture import _all_imports, _files, _module_name
+from tests.test_architecture import PACKAGE, _all_imports, _files, _module_name
 
 WAITING: dict[str, str] = {}
 """Modules that nobody uses yet, with their reason."""
@@ -92,3 +95,42 @@ def test_a_door_less_leaves_its_module_out():
 def test_a_name_behind_the_door_of_a_room_leads_to_its_module():
     assert _behind_doors()["viz", "points_from_above"] == "semloc_jax.viz.point_map"
     assert "semloc_jax.viz.point_map" in unreached(_doors() - {"semloc_jax.cli.map"})
+
+
+def loaded_with(module: str) -> set[str]:
+    """What is imported with a module, libraries included, but for what stands behind doors."""
+    seen: set[str] = set()
+    ahead = [module]
+    while ahead:
+        name = ahead.pop()
+        if name not in seen:
+            seen.add(name)
+            ahead += [name.rpartition(".")[0] or name, *_at_import()[name]]
+    return seen
+
+
+@cache
+def _at_import() -> defaultdict[str, set[str]]:
+    edges: defaultdict[str, set[str]] = defaultdict(set)
+    for item in _all_imports():
+        if item.at_import and not item.for_types_only:
+            edges[item.module].add(item.target)
+    return edges
+
+
+@pytest.mark.parametrize(("module", "most"), [("semloc_jax.reports.track", 400), ("semloc_jax.reports.frames", 240)])
+def test_a_run_loads_nothing_that_only_others_need(module, most):
+    """A tracker loaded 424 modules of ours, 53 of them a simulation that only a run with faults needs."""
+    loaded = loaded_with(module)
+    heavy = {"semloc_jax.simulation", "semloc_jax.learning", "semloc_jax.explorer", "semloc_jax.mapping"}
+    assert not loaded & {*heavy, "optimistix", "lineax", "scipy.optimize", "scipy.ndimage"}
+    assert 100 < len(loaded) < most
+
+
+@pytest.mark.parametrize("verb", ["track", "localize"])
+def test_a_verb_asks_for_a_simulation_only_where_a_fault_is_wanted(verb):
+    """What `run` itself imports it loads in every run."""
+    tree = ast.parse((PACKAGE / "cli" / f"{verb}.py").read_text(encoding="utf-8"))
+    run = next(node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == "run")
+    named = {node.module for node in ast.walk(run) if isinstance(node, ast.ImportFrom)}
+    assert named and not any(loaded_with(name) & {"semloc_jax.simulation"} for name in named)

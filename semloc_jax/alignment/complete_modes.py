@@ -44,8 +44,8 @@ class ModeFinder(SearchSteps):
         ramps, in_view_px = self.by_ramps()
         solved = self.candidates(np.concatenate([self.coarse(), ramps]), in_view_px)
         Ts = np.asarray(solved.estimates.T_local_base, dtype=np.float64)
-        seen = self.observed(Ts)
-        found, rates = self._evidence_of(Ts, self.null.pieces(seen, self.image_size, self.observe_config.cell_px), None)
+        pieces = self.pieces(Ts)
+        found, rates = self._evidence_of(Ts, pieces, None)
         first = self.ridges(Ts, found, np.asarray(solved.estimates.status))
         leaders = Ts[first.best[:2]] if len(first.best) else self.T_prior[None]
         again = [*(self.aliases(T) for T in leaders), self.walked(leaders[0])]
@@ -53,12 +53,10 @@ class ModeFinder(SearchSteps):
         shifted = not_near(np.concatenate(again), Ts, ONE_TRACK)
         if len(shifted):
             more = self.candidates(shifted, in_view_px)
-            also = self.observed(np.asarray(more.estimates.T_local_base, dtype=np.float64))
+            pieces = pieces.joined(self.pieces(np.asarray(more.estimates.T_local_base, dtype=np.float64)))
             solved = jax.tree.map(lambda *leaves: np.concatenate(leaves), solved, more)
-            seen = seen.joined(also)
             Ts = np.asarray(solved.estimates.T_local_base, dtype=np.float64)
-        pieces = self.null.pieces(seen, self.image_size, self.observe_config.cell_px)
-        found, rates = self._evidence_of(Ts, pieces, None)
+            found, rates = self._evidence_of(Ts, pieces, None)
         places = self.ridges(Ts, found, np.asarray(solved.estimates.status))
         return self.finished(solved, places, rates, in_view_px)
 

@@ -4,7 +4,7 @@ In: the counts of `evidence_null`. Out: Pieces of several poses, the Rates of a 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import NamedTuple
 
@@ -69,6 +69,13 @@ class Pieces:
         known = {"pose": place[self.pose[kept]], "sample_piece": number[self.sample_piece[own]]}
         return Pieces(len(indices), **known, **rows, **samples)
 
+    def joined(self, other: "Pieces") -> "Pieces":
+        """The pieces of these poses and of others after them."""
+        later = {"pose": self.num_poses, "sample_piece": len(self.pose)}
+        pairs = {name: (getattr(self, name), getattr(other, name) + later.get(name, 0)) for name in _COLUMNS}
+        joined = {name: np.concatenate(pair) for name, pair in pairs.items()}
+        return Pieces(self.num_poses + other.num_poses, **joined)
+
     @cached_property
     def on_borders(self) -> "OnBorders":
         """The samples whose class has a border in their cell."""
@@ -77,6 +84,9 @@ class Pieces:
         piece = self.sample_piece[rows]
         away_px = np.abs(self.sample_px[rows])
         return OnBorders(self.pose[piece], border[rows], self.channel[piece], away_px, self.sample_weight[rows])
+
+
+_COLUMNS = tuple(field.name for field in fields(Pieces) if field.name != "num_poses")
 
 
 class OnBorders(NamedTuple):

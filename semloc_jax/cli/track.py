@@ -73,7 +73,6 @@ def default_settings() -> "TrackConfig":
 def run(options: Options) -> int:
     """Track, print how good it is; returns the exit code."""
     from semloc_jax.reports import track, track_faults
-    from semloc_jax.simulation.hostile import is_suite
 
     log_to_console()
     if options.others:
@@ -81,7 +80,7 @@ def run(options: Options) -> int:
     chosen, area = parse_slice(options.frames), _area(options.area)
     inputs = track.open_tracked(options, area is not None)
     plan, kept = _plan(options, area, inputs), options.kept(inputs)
-    if options.fault is not None and is_suite(options.fault):
+    if options.fault is not None and _is_suite(options.fault):
         found = track.report_faults(inputs, plan, options.fault, chosen, options.out, options.resume, kept)
         return _print_table(found)
     if options.fault is not None:
@@ -94,6 +93,12 @@ def run(options: Options) -> int:
     print(report.text)
     print(f"results: {report.folder}")
     return LOST if report.is_lost or report.tracking_share < options.min_tracking_share else OK
+
+
+def _is_suite(fault: str) -> bool:
+    from semloc_jax.simulation.hostile import is_suite  # not for a run without faults: it brings a whole simulation
+
+    return is_suite(fault)
 
 
 def _plan(options: Options, area: "Area | None", inputs: "Inputs") -> "TrackPlan":

@@ -15,7 +15,8 @@ RISK = 1e-3
 LEAST_LEVELS = (0.15, 0.25, 0.3)
 """What a fault may do that shows in nothing, as maps are surveyed and cameras are mounted to centimetres and tenths of
 a degree: lateral [m], longitudinal [m], heading [deg]. No protection level is smaller. Ours."""
-_HALVINGS = 60
+_HALVINGS = 32
+"""A bound of a metre to less than a nanometre."""
 
 
 class Causes(NamedTuple):

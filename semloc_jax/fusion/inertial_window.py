@@ -27,7 +27,6 @@ from semloc_jax.fusion.landmark_pool import LandmarkPool
 from semloc_jax.geometry import rigid
 from semloc_jax.solvers.graph import Values
 from semloc_jax.solvers.levenberg_marquardt import Damping, SolveConfig
-from semloc_jax.solvers.optimistix_loop import levenberg_marquardt
 from semloc_jax.structs import InertialNoise
 
 _LARGEST_INVERSE_DEPTH = 5.0
@@ -276,6 +275,8 @@ def _solved(
     problem: WindowProblem, values: Values, max_steps: int, least_step_sigmas: float, takes_short: bool
 ) -> _Found:
     rules = SolveConfig(least_step_sigmas, max_steps, damping=Damping(1e-6), takes_short=takes_short)
+    from semloc_jax.solvers.optimistix_loop import levenberg_marquardt  # loaded when it is traced, see there
+
     solution = levenberg_marquardt(problem, values, rules)
     left = solution.equations.reduced()
     num = len(problem.prior.touched)

@@ -46,19 +46,17 @@ def border_distances(
     fields = np.full((len(masks), len(table.channels), height, width), reach_px, np.float32)
     for camera, mask in enumerate(masks):
         bottom, right = (-size % BLOCK_PX for size in mask.shape)
-        padded = cv2.copyMakeBorder(mask, 0, bottom, 0, right, cv2.BORDER_REPLICATE)
+        layers = cv2.copyMakeBorder(cv2.LUT(mask, table.layer_numbers), 0, bottom, 0, right, cv2.BORDER_REPLICATE)
         seen = borders_of(mask)
         if seen is not None:
             _fill_seen(fields[camera], seen, mask.shape, table, stride, reach_px)
         for index, channel in enumerate(table.channels):
             if seen is not None and channel.name in seen.names:
                 continue
-            inside = np.zeros(256, np.uint8)
-            inside[list(channel.mask_ids)] = 255
-            binary = cv2.LUT(padded, inside)
-            if not cv2.countNonZero(binary):
-                continue
+            binary = cv2.compare(layers, index + 1, cv2.CMP_EQ)
             box = _within_reach(binary, reach_px)
+            if box is None:
+                continue
             distance = coarse_signed_distance(np.ascontiguousarray(binary[box]), stride, blur_px)
             top, left = (side.start // stride for side in box)
             rows, columns = -(-mask.shape[0] // stride) - top, -(-mask.shape[1] // stride) - left
@@ -80,9 +78,12 @@ def _fill_seen(
             fields[index, :rows, :columns] = near
 
 
-def _within_reach(binary: np.ndarray, reach_px: float) -> tuple[slice, slice]:
-    """The part of a layer, at multiples of BLOCK_PX, outside of which every pixel is farther from it than the reach."""
+def _within_reach(binary: np.ndarray, reach_px: float) -> tuple[slice, slice] | None:
+    """The part of a layer, at multiples of BLOCK_PX, outside of which every pixel is farther from it than the reach;
+    None where the layer is empty."""
     x, y, width, height = cv2.boundingRect(binary)
+    if not width:
+        return None
     # Two pixels more: the smoothing moves a border by a share of one.
     beyond = reach_px + 2.0
     rows, columns = (

@@ -84,6 +84,14 @@ class ClassTable:
         return np.array([self.channel_of(label) for label in ElementClass], np.int32)
 
     @property
+    def layer_numbers(self) -> np.ndarray:
+        """For each mask id one more than its channel, 0 if it has none; uint8[256]."""
+        numbers = np.zeros(256, np.uint8)
+        for index, channel in enumerate(self.channels):
+            numbers[list(channel.mask_ids)] = index + 1
+        return numbers
+
+    @property
     def unusable_ids(self) -> tuple[int, ...]:
         """Ids that hide the static world: ego body, dynamic objects, ignored pixels and 255."""
         return tuple(sorted({*self.dynamic_ids, *self.ignore_ids, *self.ego_ids, UNLABELED_ID}))

@@ -113,7 +113,7 @@ def mask_ramps(
     u = config.usable_stride
     usable = np.zeros((len(masks), -(-height // u), -(-width // u)), bool)
     padded = [_pad_to_blocks(mask) for mask in masks]
-    layers = [cv2.LUT(mask, _layer_numbers(table)) for mask in padded]
+    layers = [cv2.LUT(mask, table.layer_numbers) for mask in padded]
     for camera, mask in enumerate(masks):
         _fill_usable(usable[camera], padded[camera], mask.shape, table, config)
 
@@ -166,14 +166,6 @@ def _fill_usable(
     bad = cv2.resize(bad, (bad.shape[1] // u, bad.shape[0] // u), interpolation=cv2.INTER_AREA)
     h, w = -(-shape[0] // u), -(-shape[1] // u)
     out[:h, :w] = bad[:h, :w] == 0
-
-
-def _layer_numbers(table: ClassTable) -> np.ndarray:
-    """For each mask id one more than its channel, 0 if it has none; uint8[256]."""
-    numbers = np.zeros(256, np.uint8)
-    for index, channel in enumerate(table.channels):
-        numbers[list(channel.mask_ids)] = index + 1
-    return numbers
 
 
 def _pad_to_blocks(mask: np.ndarray) -> np.ndarray:

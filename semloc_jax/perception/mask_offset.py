@@ -26,6 +26,8 @@ _SHARP = _PAINT | {ElementClass.POLE, ElementClass.SIGN, ElementClass.TRAFFIC_LI
 _BLUR_PX = 1.5
 _REACH_PX = 5.0
 _STEP_PX = 0.25
+_AROUND_PX = 16
+"""So far around paint a mask is looked at: farther than the filters of a distance at its border reach."""
 _POINTS_PER_LAYER = 1500
 _MIN_POINTS = 200
 _TILE_PX = 48
@@ -159,28 +161,40 @@ def _distance_px(parts: list["_Edges"], whole: MaskOffset) -> float:
 def _frame_edges(image, mask, table: ClassTable, channels: Sequence[int], frame: int) -> list[_Edges]:
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     grey = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 0.7)
-    usable = ~np.isin(mask, table.unusable_ids)
+    usable = _is_none_of(mask, table.unusable_ids)
     margin = int(np.ceil(_REACH_PX)) + 2
-    usable[:margin], usable[-margin:], usable[:, :margin], usable[:, -margin:] = False, False, False, False
-    usable = cv2.erode(usable.astype(np.uint8), np.ones((2 * margin + 1, 2 * margin + 1), np.uint8))
+    usable[:margin], usable[-margin:], usable[:, :margin], usable[:, -margin:] = 0, 0, 0, 0
+    usable = cv2.erode(usable, np.ones((2 * margin + 1, 2 * margin + 1), np.uint8))
     rng = np.random.default_rng(frame)
     parts = []
     for layer in channels:
-        binary = np.where(np.isin(mask, table.channels[layer].mask_ids), 255, 0).astype(np.uint8)
-        if not binary.any():
+        binary = 255 - _is_none_of(mask, table.channels[layer].mask_ids)
+        left, top, width, height = cv2.boundingRect(binary)
+        if not width:
             continue
-        distance = signed_distance(binary, _BLUR_PX)
-        v, u = np.nonzero((np.abs(distance) < 0.5) & (usable > 0))
+        # What lies farther away than filters reach changes nothing at a border.
+        bottom, right = top + height + _AROUND_PX, left + width + _AROUND_PX
+        left, top = max(left - _AROUND_PX, 0), max(top - _AROUND_PX, 0)
+        distance = signed_distance(np.ascontiguousarray(binary[top:bottom, left:right]), _BLUR_PX)
+        v, u = np.nonzero((np.abs(distance) < 0.5) & (usable[top:bottom, left:right] > 0))
         if len(u) > _POINTS_PER_LAYER:
             chosen = rng.choice(len(u), _POINTS_PER_LAYER, replace=False)
             u, v = u[chosen], v[chosen]
         is_paint = bool(_PAINT & set(table.channels[layer].classes))
-        parts += _profiles(grey, distance, u, v, is_paint, layer, frame)
+        parts += _profiles(grey, distance, (left, top), u, v, is_paint, layer, frame)
     return parts
 
 
-def _profiles(grey, distance, u, v, is_paint: bool, layer: int, frame: int) -> list[_Edges]:
-    """Image gradient along the mask normals through the boundary pixels (u, v)."""
+def _is_none_of(mask: np.ndarray, ids: Sequence[int]) -> np.ndarray:
+    """Where a mask has none of some ids, 0 or 255."""
+    table = np.full(256, 255, np.uint8)
+    table[list(ids)] = 0
+    return cv2.LUT(mask, table)
+
+
+def _profiles(grey, distance, first: tuple[int, int], u, v, is_paint: bool, layer: int, frame: int) -> list[_Edges]:
+    """Image gradient along the mask normals through the boundary pixels (u, v) of a distance whose first pixel is
+    `first` of the image."""
     smooth = cv2.GaussianBlur(np.clip(distance, -4, 4), (0, 0), 1.0)
     normal = np.stack([smooth[v, u + 1] - smooth[v, u - 1], smooth[v + 1, u] - smooth[v - 1, u]], axis=-1) / 2.0
     length = np.linalg.norm(normal, axis=-1)
@@ -188,8 +202,9 @@ def _profiles(grey, distance, u, v, is_paint: bool, layer: int, frame: int) -> l
     good = length > 0.6
     if not good.any():
         return []
-    u, v, normal = u[good], v[good], normal[good] / length[good, None]
-    boundary = np.stack([u, v], axis=-1) - distance[v, u][:, None] * normal
+    normal, away = normal[good] / length[good, None], distance[v[good], u[good]]
+    u, v = u[good] + first[0], v[good] + first[1]
+    boundary = np.stack([u, v], axis=-1) - away[:, None] * normal
     points = boundary[:, None] + _places()[None, :, None] * normal[:, None]
     profile = cv2.remap(grey, points.astype(np.float32), None, cv2.INTER_LINEAR)
     slope = np.gradient(profile, _STEP_PX, axis=1)

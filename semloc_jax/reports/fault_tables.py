@@ -15,7 +15,6 @@ from scipy.special import ndtri
 from semloc_jax import viz
 from semloc_jax.evaluation.metrics import ALERT_LIMITS
 from semloc_jax.reports.tables import write_csv
-from semloc_jax.simulation.hostile import suite
 from semloc_jax.storage import reading
 from semloc_jax.viz.tracking import IntegrityErrors, stanford_diagram
 
@@ -110,6 +109,8 @@ def reliability(errors: np.ndarray, sigmas: np.ndarray) -> list[tuple[float, ...
 
 def _read(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Errors, levels, sigmas [n 3] and who was TRACKING [n], of the rows that count."""
+    from semloc_jax.simulation.hostile import suite  # a run without faults does without the 50 modules of a simulation
+
     apart = {row.fault for row in suite() if row.apart}
     with reading(f"table {path}"), path.open(newline="", encoding="utf-8") as file:
         lines = [line for line in list(csv.reader(file))[1:] if line[0] not in apart]

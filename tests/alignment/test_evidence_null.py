@@ -181,3 +181,13 @@ def test_poses_that_see_nothing_at_all_have_no_pieces():
     found = null.evidence(pieces, rates)
     assert len(pieces.pose) == 0 and found.nats.tolist() == found.observations.tolist() == [0.0, 0.0]
     assert null.total_nats(pieces, rates).tolist() == [0.0, 0.0]
+
+
+def test_pieces_of_poses_one_after_another_are_those_of_all_at_once():
+    null = null_of()
+    seen = [SeenSamples.of(scene(num, 160, seed)[0]) for num, seed in ((3, 8), (2, 9))]
+    one, other = (null.pieces(part, SIZE, CELL_PX) for part in seen)
+    both = null.pieces(seen[0].joined(seen[1]), SIZE, CELL_PX)
+    for name in ("num_poses", "pose", "channel", "block", "observations", "bin_share", "sample_piece", "sample_px"):
+        np.testing.assert_array_equal(getattr(one.joined(other), name), getattr(both, name), err_msg=name)
+    assert both.num_poses == 5 and both.sample_piece.max() == len(both.pose) - 1

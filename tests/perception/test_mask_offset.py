@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from semloc_jax.errors import SemlocError
-from semloc_jax.perception import MaskOffset, estimate_mask_offset, load_class_table, read_mask
+from semloc_jax.perception import MaskOffset, estimate_mask_offset, load_class_table, mask_offset, read_mask
 from semloc_jax.perception.mask_offset import offsets_of_cameras
 
 DRIVE = load_class_table("drive")
@@ -74,6 +74,20 @@ def test_mistakes_are_named():
         estimate_mask_offset(images(1), [mask.T], DRIVE)
     with pytest.raises(SemlocError, match="only 0 mask boundary points"):
         estimate_mask_offset(images(1), [mask], DRIVE)
+
+
+def test_edges_are_those_of_the_whole_mask_though_only_what_is_around_paint_is_looked_at(monkeypatch):
+    mask = np.where(bars(3) >= 0.5, 10, 1).astype(np.uint8)
+    mask[:, : WIDTH // 2] = 1
+    known = images(4)[3], mask, DRIVE, range(len(DRIVE.channels)), 0
+    found = {}
+    for around_px in (mask_offset._AROUND_PX, WIDTH, 0):
+        monkeypatch.setattr(mask_offset, "_AROUND_PX", around_px)
+        found[around_px] = mask_offset._frame_edges(*known)
+    near, whole, too_near = found.values()
+    assert sum(len(part.layer) for part in near) > 200
+    np.testing.assert_equal(near, whole)
+    assert not np.array_equal(too_near[0].gradient, whole[0].gradient)
 
 
 @pytest.mark.data

@@ -18,13 +18,13 @@ def faults(num_bytes):
         np.ones(num_bytes // 8)
     return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
 
-faults(1 << 21)
-print(faults(1 << 21), faults(1 << 23))
+faults(1 << 23)
+print(faults(1 << 23), faults(1 << 26))
 """
 
 
 def test_arrays_of_megabytes_use_the_same_pages_again_and_larger_ones_are_given_back():
-    """20 arrays of 2 MB, of 512 pages each, and of 8 MB, of 2,048."""
+    """20 arrays of 8 MB, of 2,048 pages each, and of 64 MB."""
     done = subprocess.run([sys.executable, "-c", _FAULTS], capture_output=True, text=True)
     if done.returncode == 77:
         pytest.skip("another C library")

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import linear_sum_assignment
 
 from semloc_jax.alignment.explicit.pairs import PAIRS, Match
 from semloc_jax.alignment.explicit.prediction import Prediction
@@ -48,6 +47,8 @@ def associated(prediction: Prediction, sights: Sequence[ShapeSight]) -> list[Mat
 def _chosen(costs: Float[np.ndarray, "a b"], is_one_to_one: bool) -> list[tuple[int, int]]:
     """Pairs of rows and columns, infinite ones left out."""
     if is_one_to_one:
+        from scipy.optimize import linear_sum_assignment  # with it come SciPy's Fourier transforms and sparse graphs
+
         rows, columns = linear_sum_assignment(np.minimum(costs, _NONE))
     else:
         rows, columns = np.arange(len(costs)), costs.argmin(axis=1)
