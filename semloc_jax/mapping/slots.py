@@ -19,7 +19,8 @@ _OPPOSITE_DEG, _OPPOSITE_M = 3.0, 0.3
 """Dividers that face each other across a back line lie on one line."""
 _BACK_TO_BACK_M = (8.5, 13.0)
 """From the mouth of a slot to that of the slot behind it."""
-_SAME_DEPTH_M = 0.15
+_SAME_DEPTH_M, _SAME_BY_ENDS_M = 0.15, 0.3
+"""Depths nearer than this are one: by mouths back to back, and by where dividers end, which wear and vehicles hide."""
 
 
 @dataclass(frozen=True)
@@ -321,8 +322,9 @@ def _depth_of(
 ) -> float | None:
     """Depth of a slot: the typical one of its type, where what it shows itself is not clearly another one."""
     own = [half for divider in pair if (half := shared[kind, divider.id]) is not None]
+    same_m = _SAME_DEPTH_M if own else _SAME_BY_ENDS_M
     own = own or [d.length_m for d in pair if _is_deep(kind, d, config)]
-    if not own or (typical_m is not None and abs(np.mean(own) - typical_m) < _SAME_DEPTH_M):
+    if not own or (typical_m is not None and abs(np.mean(own) - typical_m) < same_m):
         return typical_m
     return float(np.mean(own))
 
