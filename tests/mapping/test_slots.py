@@ -107,9 +107,10 @@ def test_slots_along_the_aisle_do_not_meet_those_behind_them():
 
 def test_slots_of_a_type_are_as_deep_as_most_but_for_those_that_are_clearly_not():
     far = [line(f"far_{k}", (20 + 2.5 * k, 0.0), (20 + 2.5 * k, 4.6)) for k in range(2)]
-    lines = [*row(4, 2.5, 5.2), line("short", (10.0, 0.0), (10.0, 5.12)), *far]
+    deep = [line(f"deep_{k}", (40 + 2.5 * k, 0.0), (40 + 2.5 * k, 5.4)) for k in range(2)]  # ends told 0.2 m off
+    lines = [*row(4, 2.5, 5.2), line("short", (10.0, 0.0), (10.0, 5.12)), *far, *deep]
     depths = {round(float(e.points[0, 0]), 1): np.linalg.norm(e.points[2] - e.points[1]) for e, _ in slots_of(lines)}
-    assert depths == pytest.approx({0.0: 5.2, 2.5: 5.2, 5.0: 5.2, 7.5: 5.2, 20.0: 4.6}, abs=1e-6)
+    assert depths == pytest.approx({0.0: 5.2, 2.5: 5.2, 5.0: 5.2, 7.5: 5.2, 20.0: 4.6, 40.0: 5.2}, abs=1e-6)
 
 
 def test_lines_at_other_distances_and_angles_hold_nothing():
