@@ -186,8 +186,9 @@ def test_the_eyes_for_garages_see_slot_lines_and_pillars():
     before, now = ({score.name: score for score in class_scores(eyes, images)} for eyes in (for_roads, for_garages))
     assert before["pillar"].recall == 0.0 and now["pillar"].recall > 0.15
     assert now["pillar"].error_px < 0.5 * before["pillar"].error_px
-    assert now["road_paint"].error_px < 0.7 * before["road_paint"].error_px
-    assert now["road_paint"].precision > 1.5 * before["road_paint"].precision
+    assert now["road_paint"].error_px < min(2.0, 0.8 * before["road_paint"].error_px)
+    assert now["road_paint"].precision > 1.25 * before["road_paint"].precision
+    assert now["road_paint"].recall > 1.5 * before["road_paint"].recall
 
 
 @pytest.mark.parametrize("path", [SHIPPED, SHIPPED_GARAGE], ids=["net", "net:garage"])
