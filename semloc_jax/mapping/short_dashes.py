@@ -1,7 +1,7 @@
 """Dashes that are shorter than a stroke can be followed: rows of spots of paint (room: mapping; host).
 
 In: share of looks that show paint, by cell. Out: a PaintTrace for each spot of a row.
-One spot may be dirt or a piece of something; studs and short dashes stand in rows, alike and evenly apart.
+One spot may be dirt or a piece of something; studs and short dashes stand in rows, alike and on one line.
 """
 
 from typing import NamedTuple
