@@ -33,7 +33,13 @@ from semloc_jax.structs import SolveStatus
 
 _widened = stored_program()(widened)
 _BESIDE = 0.3
-"""Poses that are solved to the end are so many units apart."""
+"""Poses of one optimum that are solved to the end are so many units apart."""
+
+
+def beside_and_apart(Ts: np.ndarray, log_weight: np.ndarray, keep: int) -> np.ndarray:
+    """Rows of the poses of one place to solve to the end, int[k]: some beside the best one, and the best of each other
+    optimum. A place is as long as a street, and all that is beside the best one may be beside the wrong one."""
+    return np.unique(np.concatenate([apart(Ts, log_weight, keep, units) for units in (_BESIDE, ONE_PLACE)]))
 
 
 class ModeFinder(SearchSteps):
@@ -74,9 +80,7 @@ class ModeFinder(SearchSteps):
             return FoundModes((), SolveStatus.NO_EVIDENCE, 0)
         best = Ts[places.best[0]]
         own = np.flatnonzero((places.home == 0) & (places.log_weight > -config.within_nats))
-        # Poses beside the best one, and the best of each other optimum of its place: a place is as long as a street.
-        some = [apart(Ts[own], places.log_weight[own], config.num_final, units) for units in (_BESIDE, ONE_PLACE)]
-        own = own[np.unique(np.concatenate(some))]
+        own = own[beside_and_apart(Ts[own], places.log_weight[own], config.num_final)]
         covariance = np.asarray(solved.estimates.covariance[places.best[0]], dtype=np.float64)
         restarts = best @ along_weak(covariance, config.lever_m, config.restarts, config.restart_step_m)
         centre = np.asarray(self.road.place(best[None])[0], np.float32)

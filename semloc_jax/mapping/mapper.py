@@ -320,15 +320,14 @@ def road_height(
     def height_of(xy_map: Float[np.ndarray, "n 2"]) -> np.ndarray:
         # The mean of a few neighbours takes the sway of the springs out.
         k = min(9, len(Ts_map_base))
-        T = Ts_map_base[tree.query(xy_map, k=[*range(1, k + 1)])[1]]
+        rows = tree.query(xy_map, k=[*range(1, k + 1)])[1]
+        T = Ts_map_base[rows]
         normal = T[..., :3, 2]
         offset = xy_map[:, None] - T[..., :2, 3]
         height_m = (T[..., 2, 3] - (normal[..., :2] * offset).sum(axis=-1) / normal[..., 2]).mean(axis=1)
         if profile is None:
             return height_m
-        nearest = tree.query(xy_map)[1]
-        left = Ts_map_base[nearest, :2, 1]
-        return height_m + profile.at(nearest, ((xy_map - Ts_map_base[nearest, :2, 3]) * left).sum(axis=1))
+        return height_m + profile.at(rows[:, 0], (offset[:, 0] * T[:, 0, :2, 1]).sum(axis=1))
 
     return height_of
 

@@ -18,7 +18,8 @@ _LANE_M = 1.75
 """Half of the own lane, which is the plane that the wheels stand on."""
 _BIN_M = 1.5
 """Looks at this width of the road tell one height."""
-_HEIGHTS_M = np.arange(-0.6, 0.601, 0.025)
+_STEP_M = 0.025
+_HEIGHTS_M = np.arange(-0.6, 0.601, _STEP_M)
 _APART_M = 1.5
 """Two looks from nearer places meet at any height."""
 _MEETS_M = 0.12
@@ -31,8 +32,8 @@ _LEAST_CONTRAST = 2.0
 _TOLD_SIGMA_M = 0.03
 _SLOPE_SIGMA, _BEND_SIGMA = 0.1, 0.05
 """Slopes across roads, and by how much they change within a knot."""
-_PLANE_M = 0.06
-"""A profile that stays within two sigmas of the plane is the plane."""
+_PLANE_M = 2.0 * _TOLD_SIGMA_M
+"""A profile that stays as near to the plane is the plane."""
 _STRETCH_M = 100.0
 """Way along which one profile is told, since vehicles pitch and few marks scatter; half of it from one to the next."""
 
@@ -106,7 +107,8 @@ def _height_where_looks_meet(looks: MarkLooks, Ts_map_base: np.ndarray) -> float
     # The top of a parabola through the best and its neighbours.
     before, top, after = met[best - 1 : best + 2]
     bend = before - 2.0 * top + after
-    return float(_HEIGHTS_M[best] + (0.5 * (before - after) / bend if bend < 0.0 else 0.0) * np.diff(_HEIGHTS_M[:2])[0])
+    steps = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
+    return float(_HEIGHTS_M[best] + steps * _STEP_M)
 
 
 def _fitted(told: Float[np.ndarray, "m 2"]) -> np.ndarray | None:

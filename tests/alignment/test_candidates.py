@@ -1,10 +1,12 @@
-"""Solves of many starts: each through cameras of its own, as it would be alone."""
+"""Solves of many starts: each through cameras of its own, as it would be alone; which of them are solved to the end."""
 
 import jax
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from semloc_jax.alignment.candidates import planar
+from semloc_jax.alignment.candidates import apart, planar
+from semloc_jax.alignment.complete_modes import beside_and_apart
 from semloc_jax.alignment.frame_localizer import FrameLocalizer
 from semloc_jax.alignment.pose_prior import PosePrior
 from semloc_jax.cameras.other_lenses import longer
@@ -32,3 +34,15 @@ def test_starts_through_several_rigs_at_once_end_as_through_each_alone():
     stated_m, longer_m, shorter_m = together.estimates.T_local_base[::2, 0, 3] - steps.T_prior[0, 3]
     assert abs(stated_m) < 0.08  # few samples
     assert longer_m < stated_m - 0.1 and shorter_m > stated_m + 0.1
+
+
+def test_another_optimum_of_the_best_place_is_solved_to_the_end():
+    """A real frame: four poses beside one that is a stud off weighed more than the right one, 0.6 m and 1.3 deg away,
+    before they were solved to the end."""
+    along_m, turn_deg = np.array([0.0, -0.75, -0.18, -0.9, -0.55, 0.61]), np.array([1.7, 1.4, 1.5, 1.7, 1.2, 0.4])
+    Ts = np.tile(np.eye(4), (6, 1, 1))
+    Ts[:, :3, :3] = Rotation.from_euler("z", turn_deg[:, None], degrees=True).as_matrix()
+    Ts[:, 0, 3] = along_m
+    log_weight = np.array([0.0, -0.5, -0.7, -0.9, -1.1, -1.7])
+    assert 5 not in apart(Ts, log_weight, 4, 0.3)
+    assert {0, 1, 5} <= set(beside_and_apart(Ts, log_weight, 4).tolist())

@@ -95,7 +95,7 @@ def test_a_place_that_lies_lower_is_looked_at_where_it_is():
 
 
 def test_a_mask_shows_the_middle_of_a_short_mark_and_nothing_else():
-    """A spot of 0.3 m at 5 m; a long line, a spot at the rim of a vehicle and one at the border say nothing."""
+    """A spot of 0.3 m at 5 m; a long line, a spot beside a vehicle and one that the border cuts say nothing."""
     camera = camera_from_K([[600.0, 0, 399.5], [0, 600.0, 199.5], [0, 0, 1]], (800, 600))
     T_base_cam = mounted(tuple(EYE))
     mask = np.ones((600, 800), np.uint8)
@@ -112,6 +112,7 @@ def test_a_mask_shows_the_middle_of_a_short_mark_and_nothing_else():
     paint(square(7.5, -1.0))
     paint(square(7.5, -1.35, 0.2), 7)
     paint(np.array([[6.0, 2.0], [12.0, 2.0], [12.0, 2.15], [6.0, 2.15]]))
+    mask[400:412, :9] = DASHED
     looks = MarkLooks.of([(3, mask, RayTable.of(camera, T_base_cam))], load_class_table("drive"))
     assert looks.frame.tolist() == [3]
     np.testing.assert_allclose(looks.on_plane(0.0)[0], [7.0, 1.0, 0.0], atol=0.06)
